@@ -120,6 +120,7 @@ class Problem:
             budget=bt.Budget(
                 trials=evaluations,
                 initial_trials=budget["initial_trials"],
+                drawn_contexts=budget["drawn_contexts"],
                 evaluations=evaluations,
             ),
             seed=instance,

@@ -207,8 +207,9 @@ def constrained_improvement(
     surrogates
         Models of all trials.
     incumbent
-        Cost to improve on: the lowest posterior mean among the points believed feasible. If None,
-        the function has no improvement term and excludes evaluated points.
+        Cost to improve on, on the scale of the model's predictions: the lowest posterior mean among
+        the points believed feasible. If None, the function has no improvement term and excludes
+        evaluated points.
     avoid
         Largest probability of a failure; points above it are excluded, and those where an outlier
         is more probable than `OUTLYING`. With 1.0 none is.
@@ -254,8 +255,9 @@ def best_at_data(model: Model, feasible: NDArray[np.bool_]) -> float | None:
     Returns
     -------
     float or None
-        In the unit of the response; None if no point is feasible.
+        On the scale of the model's predictions; None if no point is feasible.
     """
     if not feasible.any():
         return None
-    return float(model.predict_mean(model.points[feasible]).min())
+    mean, _ = model.predict(model.points[feasible])
+    return float(mean.min())

@@ -149,6 +149,10 @@ class CodedModel:
         """Return the mean (m,) alone at x (m, d)."""
         return self.inner.predict_mean(self.coding.encode(x))
 
+    def restore(self, z: ArrayLike) -> Array:
+        """Return values on the scale of predictions in the response's unit, shape as `z`."""
+        return self.inner.restore(z)
+
     def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the noise-free model; the variance is 0 at `points`."""
         return self.inner.predict_reinterpolated(self.coding.encode(x))

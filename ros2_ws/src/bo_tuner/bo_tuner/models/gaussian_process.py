@@ -220,6 +220,10 @@ class GaussianProcess:
         mean: Array = self.standardization.shift + self.standardization.scale * (cross @ self.alpha)
         return mean
 
+    def restore(self, z: ArrayLike) -> Array:
+        """Return `z`: predictions are in the response's unit."""
+        return np.asarray(z, dtype=np.float64)
+
     def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return as `predict`, by the noise-free model through the posterior means at the data.
 

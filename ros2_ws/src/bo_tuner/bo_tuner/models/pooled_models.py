@@ -18,7 +18,7 @@ import numpy as np
 
 from bo_tuner.models.bias import Comparison
 from bo_tuner.models.censoring import Censored
-from bo_tuner.models.compression import Compression
+from bo_tuner.models.compression import NO_COMPRESSION, Compression
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE, log_feasibility
 from bo_tuner.models.context_process import ContextProcess, ContextProcesses
 from bo_tuner.models.covariates import Covariates, simulated_in
@@ -42,9 +42,15 @@ from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import FAILURES, OBJECTIVE
 from bo_tuner.study.limit_kinds.limited import Limited
-from bo_tuner.study.parts import LOG
+from bo_tuner.study.parts import LOG, Objective
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Context, Trial, TrialState, pooled
+
+KNEE = 0.25
+"""Quantile of the costs, where one run tells all, beyond which high ones are compressed.
+
+Costs that span orders of magnitude leave a process nothing to see of the low ones.
+"""
 
 EXPECTED_OVER = 256
 """Number of contexts, the same in every fit, that an expectation is taken over."""
@@ -179,23 +185,36 @@ class PooledModels:
 
     def _costs(self, data: "_Data", *, several: bool) -> dict[str, ExpectedObjective]:
         """Return the models of the costs by metric: of all objectives, or of the first alone."""
-        study, fitting = data.fitting.study, data.fitting
+        study = data.fitting.study
         costs: dict[str, ExpectedObjective] = {}
         for objective in study.objectives if several else (study.objective,):
-            x, c, y = data.observations(objective.metric)
-            censored = None
-            if objective.sign > 0.0:
-                # Of what is maximized a lower bound is one that the cost stays below.
-                known = fitting.censored_observations(data.trials, objective.metric)
-                censored = known.on_scale(objective.to_cost)
             name = f"{OBJECTIVE}_{objective.metric}" if costs else OBJECTIVE
-            runs = x, c, objective.to_cost(y)
-            errors = data.errors(objective.metric, y, objective.to_cost)
-            process = data.process(
-                self.processes, name, objective.metric, runs, censored, objective.from_cost, errors
-            )
-            costs[objective.metric] = ExpectedObjective(process, data.over, objective, data.tried)
+            costs[objective.metric] = self._cost(data, objective, name, several=several)
         return costs
+
+    def _cost(
+        self, data: "_Data", objective: Objective, name: str, *, several: bool
+    ) -> ExpectedObjective:
+        """Return the model of a cost."""
+        metric, fitting = objective.metric, data.fitting
+        x, c, y = data.observations(metric)
+        cost = objective.to_cost(y)
+        compression = NO_COMPRESSION
+        if fitting.study.a_run_tells_all and data.covariates.simulated is None and not several:
+            compression = Compression.of(cost, float(np.quantile(cost, KNEE)))
+
+        def apply(values: Array) -> Array:
+            return compression.apply(objective.to_cost(values))
+
+        censored = None
+        if objective.sign > 0.0:
+            # Of what is maximized a lower bound is one that the cost stays below.
+            censored = fitting.censored_observations(data.trials, metric).on_scale(apply)
+        runs, errors = (x, c, compression.apply(cost)), data.errors(metric, y, apply)
+        process = data.process(
+            self.processes, name, metric, runs, censored, objective.from_cost, errors
+        )
+        return ExpectedObjective(process, data.over, objective, data.tried, compression)
 
     def _constraints(self, data: "_Data") -> dict[str, PooledResponse]:
         """Return the limits, with the models of their responses, by name."""

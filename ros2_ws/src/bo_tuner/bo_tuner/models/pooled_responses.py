@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from bo_tuner.models.compression import NO_COMPRESSION
+from bo_tuner.models.compression import NO_COMPRESSION, Compression
 from bo_tuner.models.constraints import LimitedResponse
 from bo_tuner.models.context_process import ContextProcess
 from bo_tuner.models.model_scale import ModelScale
@@ -43,6 +43,8 @@ class ExpectedObjective:
     f(x, c) the process of log C and σ² its noise, E[C] is the mean of exp(f + σ²/2) over the
     contexts. The variance is that of the mean of f over the contexts.
 
+    Predictions are on the scale of `compression`, means alone in the cost's unit.
+
     Attributes
     ----------
     process
@@ -53,12 +55,15 @@ class ExpectedObjective:
         The study's; says the scale.
     tried : tuple of ndarray, shapes (p, d) and (p,), or None
         The parameter sets that have runs, and how many, where the process knows others, too.
+    compression
+        Scale of the process, which a cost has in a single context only.
     """
 
     process: ContextProcess
     contexts: Array
     objective: Objective
     tried: tuple[Array, Array] | None = None
+    compression: Compression = NO_COMPRESSION
 
     @property
     def points(self) -> Array:  # noqa: D102
@@ -91,10 +96,17 @@ class ExpectedObjective:
     def predict(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the cost at x (m, d)."""
         points = np.asarray(x, dtype=np.float64)
-        return self.predict_mean(points), self.process.variance_of_mean(points, self.contexts)
+        return self._mean(points), self.process.variance_of_mean(points, self.contexts)
 
     def predict_mean(self, x: ArrayLike) -> Array:
-        """Return the mean (m,) alone at x (m, d)."""
+        """Return the mean (m,) alone at x (m, d), in the cost's unit."""
+        return self.restore(self._mean(x))
+
+    def restore(self, z: ArrayLike) -> Array:
+        """Return costs on the scale of predictions in the cost's unit, shape as `z`."""
+        return self.compression.restore(z)
+
+    def _mean(self, x: ArrayLike) -> Array:
         cost = self.process.means(np.asarray(x, dtype=np.float64), self.contexts)
         if self.objective.scale != LOG:
             linear: Array = cost.mean(axis=1)

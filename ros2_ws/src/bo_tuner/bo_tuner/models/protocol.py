@@ -39,6 +39,9 @@ class Fitted(Protocol):
 class Model(Fitted, Protocol):
     """Posterior of a response over the unit cube.
 
+    What it predicts may be on a scale of its own, which increases with the response; `predict_mean`
+    is in the response's unit.
+
     Attributes
     ----------
     points : ndarray, shape (n, d)
@@ -46,9 +49,9 @@ class Model(Fitted, Protocol):
     counts : ndarray, shape (n,)
         Number of observations at each point.
     scale : float
-        Spread of the responses, in their unit.
+        Spread of the responses, on the scale of predictions.
     noise_variance : float
-        Variance of one observation's noise, in the squared unit of the response.
+        Variance of one observation's noise, on the scale of predictions.
     """
 
     @property
@@ -71,6 +74,9 @@ class Model(Fitted, Protocol):
 
     def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the noise-free model; the variance is 0 at `points`."""
+
+    def restore(self, z: ArrayLike) -> Array:
+        """Return values on the scale of predictions in the response's unit, shape as `z`."""
 
 
 class FitModel(Protocol):

@@ -90,6 +90,10 @@ class ScalarizedObjective:
         mean, variance = self.predict(x)
         return mean, np.where(self.costs[0].evaluated(x), 0.0, variance)
 
+    def restore(self, z: ArrayLike) -> Array:
+        """Return `z`: the cost of a compromise has no unit."""
+        return np.asarray(z, dtype=np.float64)
+
     def variance_of_run(self, x: ArrayLike) -> Array:
         """Return the variance (m,) of the cost of one run in a drawn context at x (m, d)."""
         variances = np.column_stack([cost.variance_of_run(x) for cost in self.costs])

@@ -110,7 +110,8 @@ class AcquisitionSearch:
     feasible : ndarray of bool, shape (n,)
         Which of the n points in the objective's data are believed feasible; n = 0 without a model.
     incumbent : float or None
-        Lowest posterior mean of the cost at the feasible points; None if there are none.
+        Lowest posterior mean of the cost at the feasible points, on the scale of predictions; None
+        if there are none.
     """
 
     def __init__(
@@ -343,7 +344,7 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
 
 
 def lowest_believed(surrogates: Surrogates) -> float | None:
-    """Return the lowest posterior mean of the cost of all that is believed feasible, or None."""
+    """Return the lowest posterior mean of what is believed feasible, as `best_at_data`."""
     model = surrogates.objective
     return None if model is None else best_at_data(model, _believed_feasible(surrogates, model))
 

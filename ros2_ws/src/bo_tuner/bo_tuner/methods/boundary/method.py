@@ -164,15 +164,16 @@ class Boundary(Method):
         if model is None or best is None or not best.believed_feasible:
             return None
         search = AcquisitionSearch(provable(models, self.ahead), space, self.acquisition, rng)
-        search.incumbent = float(study.objective.to_cost(best.objective))
+        x = space.to_cube(best.trial.parameters)[None]
+        search.incumbent = float(model.predict(x)[0][0])
         maximum = search.maximize()
         if maximum.log_gain is None:
             return None
-        x = space.to_cube(best.trial.parameters)[None]
         complete = EvaluationState.COMPLETE
         evaluations = sum(e.outcome.state is complete for e in best.trial.evaluations)
         noise = float(np.sqrt(model.variance_of_run(x)[0] / evaluations))
-        return Outlook(search.incumbent, float(np.exp(maximum.log_gain)), noise)
+        cost = float(study.objective.to_cost(best.objective))
+        return Outlook(cost, float(np.exp(maximum.log_gain)), noise)
 
     def answer_search(
         self, study: Study, trials: Sequence[Trial], most: int | None = None

@@ -173,7 +173,7 @@ class SafeOptimization(BayesianOptimization[PooledSurrogates]):
         search = AcquisitionSearch(surrogates, self.space, self._acquisition, rng)
         if surrogates.objective is not None:
             points = self.space.cube_of(trial.parameters for trial in kept)
-            search.incumbent = float(surrogates.objective.predict_mean(points).min())
+            search.incumbent = float(surrogates.objective.predict(points)[0].min())
         goal = search.maximize().position
         reach = Reach.of(self.study, kept, self._how.travel, trust)
         safe_set = SafeSet(surrogates, trust * self._how.risk)
