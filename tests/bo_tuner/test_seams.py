@@ -18,6 +18,7 @@ from bo_tuner.methods.recommendation import Recommendation
 from bo_tuner.methods.registry import METHODS
 from bo_tuner.methods.searches import SearchRule, searches_of
 from bo_tuner.metrics.source import MissingMetricError
+from bo_tuner.models.compression import NO_COMPRESSION
 from bo_tuner.models.pooled_models import PooledModels
 from bo_tuner.optimizers.base import ACQUISITION, SPACE_FILLING, DesignedOptimizer, Proposal
 from bo_tuner.optimizers.ranking import Ranking
@@ -107,6 +108,7 @@ class NearestMean:
         return cls(points, counts, means, float(np.std(y)) or 1.0)
 
     fitted = 0
+    compression = NO_COMPRESSION
 
     @property
     def length_scales(self):
@@ -121,9 +123,6 @@ class NearestMean:
 
     def predict_reinterpolated(self, x):
         return self.predict(x)
-
-    def restore(self, z):
-        return np.asarray(z)
 
 
 class TestSurrogate:

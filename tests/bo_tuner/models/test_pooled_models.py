@@ -44,7 +44,7 @@ def test_where_a_run_tells_all_high_costs_are_compressed(sign):
     # Means are in the metric's unit whatever the scale.
     means = study.objective.from_cost(model.predict_mean(x))
     assert means == pytest.approx(sign * truth, rel=0.05, abs=0.01)
-    assert model.restore(predicted) == pytest.approx(sign * means)
+    assert model.compression.restore(predicted) == pytest.approx(sign * means)
 
 
 def test_costs_with_noise_are_as_they_are():

@@ -198,7 +198,9 @@ def _predicted(study: Study, models: Surrogates, x: Array) -> Iterator[Expected]
     if models.objective is not None and len(study.objectives) == 1:
         mean, variance = models.objective.predict(x)
         half = reach * np.sqrt(variance)
-        costs = models.objective.restore(np.concatenate([mean, mean - half, mean + half]))
+        costs = models.objective.compression.restore(
+            np.concatenate([mean, mean - half, mean + half])
+        )
         ends = study.from_predicted_cost(costs)
         yield _expected(study, study.objective.metric, ends)
     for name, limit in models.constraints.items():

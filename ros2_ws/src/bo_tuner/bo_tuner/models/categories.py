@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner.models.compression import Compression
 from bo_tuner.models.hyperpriors import Hyperpriors
 from bo_tuner.models.protocol import FitModel, Model
 from bo_tuner.numerics.arrays import Array
@@ -134,6 +135,10 @@ class CodedModel:
         return self.inner.noise_variance
 
     @property
+    def compression(self) -> Compression:  # noqa: D102
+        return self.inner.compression
+
+    @property
     def warm_start(self) -> tuple[float, ...]:  # noqa: D102
         return self.inner.warm_start
 
@@ -148,10 +153,6 @@ class CodedModel:
     def predict_mean(self, x: ArrayLike) -> Array:
         """Return the mean (m,) alone at x (m, d)."""
         return self.inner.predict_mean(self.coding.encode(x))
-
-    def restore(self, z: ArrayLike) -> Array:
-        """Return values on the scale of predictions in the response's unit, shape as `z`."""
-        return self.inner.restore(z)
 
     def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the noise-free model; the variance is 0 at `points`."""

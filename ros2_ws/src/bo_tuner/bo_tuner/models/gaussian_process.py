@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
+from bo_tuner.models.compression import NO_COMPRESSION, Compression
 from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors
 from bo_tuner.models.kernel import (
     MEAN_SD,
@@ -68,6 +69,11 @@ class GaussianProcess:
     factor: Array
     alpha: Array
     warnings: tuple[str, ...] = ()
+
+    @property
+    def compression(self) -> Compression:
+        """None: predictions are in the response's unit."""
+        return NO_COMPRESSION
 
     @classmethod
     def fit(
@@ -219,10 +225,6 @@ class GaussianProcess:
         cross = latent_covariance(self.hyperparameters, self._checked(x), self.data.x)
         mean: Array = self.standardization.shift + self.standardization.scale * (cross @ self.alpha)
         return mean
-
-    def restore(self, z: ArrayLike) -> Array:
-        """Return `z`: predictions are in the response's unit."""
-        return np.asarray(z, dtype=np.float64)
 
     def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return as `predict`, by the noise-free model through the posterior means at the data.

@@ -100,11 +100,7 @@ class ExpectedObjective:
 
     def predict_mean(self, x: ArrayLike) -> Array:
         """Return the mean (m,) alone at x (m, d), in the cost's unit."""
-        return self.restore(self._mean(x))
-
-    def restore(self, z: ArrayLike) -> Array:
-        """Return costs on the scale of predictions in the cost's unit, shape as `z`."""
-        return self.compression.restore(z)
+        return self.compression.restore(self._mean(x))
 
     def _mean(self, x: ArrayLike) -> Array:
         cost = self.process.means(np.asarray(x, dtype=np.float64), self.contexts)

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner.models.compression import Compression
 from bo_tuner.models.hyperpriors import Hyperpriors
 from bo_tuner.numerics.arrays import Array
 
@@ -39,8 +40,7 @@ class Fitted(Protocol):
 class Model(Fitted, Protocol):
     """Posterior of a response over the unit cube.
 
-    What it predicts may be on a scale of its own, which increases with the response; `predict_mean`
-    is in the response's unit.
+    It predicts on the scale of `compression`; `predict_mean` alone is in the response's unit.
 
     Attributes
     ----------
@@ -52,6 +52,8 @@ class Model(Fitted, Protocol):
         Spread of the responses, on the scale of predictions.
     noise_variance : float
         Variance of one observation's noise, on the scale of predictions.
+    compression : Compression
+        Map of responses to the scale of predictions.
     """
 
     @property
@@ -66,6 +68,9 @@ class Model(Fitted, Protocol):
     @property
     def noise_variance(self) -> float: ...  # noqa: D102
 
+    @property
+    def compression(self) -> Compression: ...  # noqa: D102
+
     def predict(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the latent response at x (m, d)."""
 
@@ -74,9 +79,6 @@ class Model(Fitted, Protocol):
 
     def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the noise-free model; the variance is 0 at `points`."""
-
-    def restore(self, z: ArrayLike) -> Array:
-        """Return values on the scale of predictions in the response's unit, shape as `z`."""
 
 
 class FitModel(Protocol):

@@ -19,6 +19,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bo_tuner.models.compression import NO_COMPRESSION, Compression
 from bo_tuner.models.pooled_responses import ExpectedObjective
 from bo_tuner.models.scalarization import Chebyshev
 from bo_tuner.numerics.arrays import Array
@@ -75,6 +76,11 @@ class ScalarizedObjective:
         """None beside those of `costs`."""
         return ()
 
+    @property
+    def compression(self) -> Compression:
+        """None: the cost of a compromise has no unit."""
+        return NO_COMPRESSION
+
     def predict(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the cost at x (m, d)."""
         means, variances = zip(*(cost.predict(x) for cost in self.costs), strict=True)
@@ -89,10 +95,6 @@ class ScalarizedObjective:
         """Return as `predict`, with a variance of 0 at `points`."""
         mean, variance = self.predict(x)
         return mean, np.where(self.costs[0].evaluated(x), 0.0, variance)
-
-    def restore(self, z: ArrayLike) -> Array:
-        """Return `z`: the cost of a compromise has no unit."""
-        return np.asarray(z, dtype=np.float64)
 
     def variance_of_run(self, x: ArrayLike) -> Array:
         """Return the variance (m,) of the cost of one run in a drawn context at x (m, d)."""

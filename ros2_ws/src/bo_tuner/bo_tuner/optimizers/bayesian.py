@@ -19,6 +19,7 @@ from bo_tuner.models.fantasies import fantasies
 from bo_tuner.models.protocol import Model
 from bo_tuner.models.surrogates import FitSurrogates, Surrogates
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.local_search import ascend
 from bo_tuner.numerics.particle_swarm import SwarmSettings, maximize
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.base import (
@@ -48,7 +49,13 @@ FEWEST = 2
 """Trials that must be more before a model tells anything, with one or two parameters."""
 
 STARTS = 8
-"""Number of particles of the swarm that start near the most promising points."""
+"""Number of the most promising points that particles of the swarm start near."""
+
+NEAR = (0.05,)
+"""Standard deviations of their distances from these, along each edge of the cube."""
+
+NEAR_LIMITS = (0.05, 1e-2, 1e-3, 1e-4)
+"""The same where limits are modelled: between them and the incumbent is hardly a gap."""
 
 SPACE_FILLING_CANDIDATES = 512
 
@@ -135,13 +142,18 @@ class AcquisitionSearch:
             # Some particles start near the points with the lowest cost, feasible ones first.
             cost = model.predict_mean(model.points)
             order = np.lexsort((cost, ~self.feasible))[:STARTS]
-            around = rng.normal(0.0, 0.05, (len(order), space.dimension))
-            self._starts = np.clip(model.points[order] + around, 0.0, 1.0)
+            near = np.array(NEAR_LIMITS if surrogates.constraints else NEAR)[:, None, None]
+            around = near * rng.normal(0.0, 1.0, (len(near), len(order), space.dimension))
+            starts = np.clip(model.points[order] + around, 0.0, 1.0)
+            self._starts = starts.reshape(-1, space.dimension)
 
     def maximize(
         self, *, avoid: float = 0.5, reinterpolate: bool = True, within: Box | None = None
     ) -> Maximum:
         """Maximize the acquisition function over the unit cube.
+
+        With limits, what is left to gain is a narrow gap beside the incumbent, which a swarm finds
+        but does not fill. Without, a maximum to many digits was worth nothing.
 
         Parameters
         ----------
@@ -173,12 +185,15 @@ class AcquisitionSearch:
             repair=repair,
             initial=starts,
         )
+        position, value = maximum.position, maximum.value
+        if self._surrogates.constraints and np.isfinite(value):
+            position, value = ascend(acquisition, position, repair)
         if not acquisition.expected or self.incumbent is None:
-            return Maximum(maximum.position, maximum.value, None)
-        gain = maximum.value
+            return Maximum(position, value, None)
+        gain = value
         if acquisition.prior is not None:
-            gain -= float(acquisition.prior(maximum.position[None])[0])
-        return Maximum(maximum.position, maximum.value, gain)
+            gain -= float(acquisition.prior(position[None])[0])
+        return Maximum(position, value, gain)
 
 
 class BayesianOptimization(DesignedOptimizer, Generic[S]):

@@ -232,7 +232,13 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         """Yield the most promising points that a few runs are likely to show feasible."""
         models = provable(surrogates, self._ahead)
         search = AcquisitionSearch(models, self.space, self._acquisition, rng)
-        search.incumbent = self._ranking.lowest_cost(surrogates, self.study, self.trials)
+        lowest, model = (
+            self._ranking.lowest_cost(surrogates, self.study, self.trials),
+            models.objective,
+        )
+        search.incumbent = None
+        if lowest is not None and model is not None:
+            search.incumbent = float(model.compression.apply(lowest))
         within = self.within(surrogates, found=lowest_believed(surrogates) is not None)
         for avoid in (self.avoid, 1.0):
             result = search.maximize(avoid=avoid, within=within)
