@@ -54,8 +54,8 @@ STARTS = 8
 NEAR = (0.05,)
 """Standard deviations of their distances from these, along each edge of the cube."""
 
-NEAR_LIMITS = (0.05, 1e-2, 1e-3, 1e-4)
-"""The same where limits are modelled: between them and the incumbent is hardly a gap."""
+NEAR_IN_GAPS = (0.05, 1e-2, 1e-3, 1e-4)
+"""The same where `leaves_gaps`."""
 
 SPACE_FILLING_CANDIDATES = 512
 
@@ -99,7 +99,7 @@ class Maximum:
 
 
 class AcquisitionSearch:
-    """Maximization of the acquisition function by a particle swarm.
+    """Maximization of the acquisition function by a particle swarm, and where it is narrow exactly.
 
     Parameters
     ----------
@@ -111,6 +111,8 @@ class AcquisitionSearch:
         Makes the acquisition function.
     rng
         Draws the starting points and the moves of the swarm.
+    narrow
+        Whether it is, see `leaves_gaps`.
 
     Attributes
     ----------
@@ -127,7 +129,10 @@ class AcquisitionSearch:
         space: SearchSpace,
         rule: AcquisitionRule,
         rng: np.random.Generator,
+        *,
+        narrow: bool = False,
     ) -> None:
+        self._narrow = narrow
         self._surrogates = surrogates
         self._space = space
         self._rule = rule
@@ -142,7 +147,7 @@ class AcquisitionSearch:
             # Some particles start near the points with the lowest cost, feasible ones first.
             cost = model.predict_mean(model.points)
             order = np.lexsort((cost, ~self.feasible))[:STARTS]
-            near = np.array(NEAR_LIMITS if surrogates.constraints else NEAR)[:, None, None]
+            near = np.array(NEAR_IN_GAPS if narrow else NEAR)[:, None, None]
             around = near * rng.normal(0.0, 1.0, (len(near), len(order), space.dimension))
             starts = np.clip(model.points[order] + around, 0.0, 1.0)
             self._starts = starts.reshape(-1, space.dimension)
@@ -151,9 +156,6 @@ class AcquisitionSearch:
         self, *, avoid: float = 0.5, reinterpolate: bool = True, within: Box | None = None
     ) -> Maximum:
         """Maximize the acquisition function over the unit cube.
-
-        With limits, what is left to gain is a narrow gap beside the incumbent, which a swarm finds
-        but does not fill. Without, a maximum to many digits was worth nothing.
 
         Parameters
         ----------
@@ -186,7 +188,7 @@ class AcquisitionSearch:
             initial=starts,
         )
         position, value = maximum.position, maximum.value
-        if self._surrogates.constraints and np.isfinite(value):
+        if self._narrow and np.isfinite(value):
             position, value = ascend(acquisition, position, repair)
         if not acquisition.expected or self.incumbent is None:
             return Maximum(position, value, None)
@@ -317,7 +319,9 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
         self, surrogates: S, rng: np.random.Generator
     ) -> Iterator[tuple[Array, str]]:
         """Yield the maximum of the acquisition function, if there is one, with its origin."""
-        search = AcquisitionSearch(surrogates, self.space, self._acquisition, rng)
+        search = AcquisitionSearch(
+            surrogates, self.space, self._acquisition, rng, narrow=leaves_gaps(self.study)
+        )
         within = self.within(surrogates, found=search.incumbent is not None)
         avoid = self.avoid
         maximum = search.maximize(avoid=avoid, within=within)
@@ -356,6 +360,15 @@ class BayesianOptimization(DesignedOptimizer, Generic[S]):
     def around(self, surrogates: S) -> Box | None:
         """Return where a first feasible parameter set is searched, None for the whole cube."""
         return None
+
+
+def leaves_gaps(study: Study) -> bool:
+    """Return whether what is left to gain is a narrow gap between the incumbent and a limit.
+
+    Where a run tells on which side of a limit it is, a swarm finds the gap, but does not fill it.
+    With noise nobody can go that close, and without limits a maximum to many digits gained nothing.
+    """
+    return study.a_run_tells_all and bool(study.constraints)
 
 
 def lowest_believed(surrogates: Surrogates) -> float | None:

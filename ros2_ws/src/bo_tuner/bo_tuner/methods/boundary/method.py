@@ -36,7 +36,7 @@ from bo_tuner.models.pooled_models import PooledModels, PooledSurrogates
 from bo_tuner.models.simulation import Simulation
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.base import Optimizer, Proposal
-from bo_tuner.optimizers.bayesian import AcquisitionSearch, latest_hyperparameters
+from bo_tuner.optimizers.bayesian import AcquisitionSearch, latest_hyperparameters, leaves_gaps
 from bo_tuner.study.study import Study
 from bo_tuner.text import percent
 from bo_tuner.trials import (
@@ -163,7 +163,9 @@ class Boundary(Method):
         best = self.ranking.first_by(models, study, trials)
         if model is None or best is None or not best.believed_feasible:
             return None
-        search = AcquisitionSearch(provable(models, self.ahead), space, self.acquisition, rng)
+        search = AcquisitionSearch(
+            provable(models, self.ahead), space, self.acquisition, rng, narrow=leaves_gaps(study)
+        )
         x = space.to_cube(best.trial.parameters)[None]
         search.incumbent = float(model.predict(x)[0][0])
         maximum = search.maximize()

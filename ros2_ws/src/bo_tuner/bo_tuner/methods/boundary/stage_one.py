@@ -40,6 +40,7 @@ from bo_tuner.optimizers.bayesian import (
     AcquisitionSearch,
     BayesianOptimization,
     PointRule,
+    leaves_gaps,
     lowest_believed,
 )
 from bo_tuner.optimizers.box import Box
@@ -231,7 +232,9 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
     ) -> Iterator[tuple[Array, str]]:
         """Yield the most promising points that a few runs are likely to show feasible."""
         models = provable(surrogates, self._ahead)
-        search = AcquisitionSearch(models, self.space, self._acquisition, rng)
+        search = AcquisitionSearch(
+            models, self.space, self._acquisition, rng, narrow=leaves_gaps(self.study)
+        )
         lowest, model = (
             self._ranking.lowest_cost(surrogates, self.study, self.trials),
             models.objective,
