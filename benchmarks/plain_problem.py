@@ -161,8 +161,8 @@ class Problem:
 
 def run(key: Key) -> dict[str, Any]:
     """Have an optimizer run its trials, and return the value that counts and the time [s]."""
-    *of_problem, optimizer = key
-    problem = Problem(*of_problem)
+    kind, dimension, evaluations, function, instance, optimizer = key
+    problem = Problem(kind, dimension, evaluations, function, instance)
     study = problem.study
     method: Method = METHODS[OWN]
     peer = None
