@@ -235,10 +235,8 @@ class BoundaryOptimization(BayesianOptimization[PooledSurrogates]):
         search = AcquisitionSearch(
             models, self.space, self._acquisition, rng, narrow=leaves_gaps(self.study)
         )
-        lowest, model = (
-            self._ranking.lowest_cost(surrogates, self.study, self.trials),
-            models.objective,
-        )
+        model = models.objective
+        lowest = self._ranking.lowest_cost(surrogates, self.study, self.trials)
         search.incumbent = None
         if lowest is not None and model is not None:
             search.incumbent = float(model.compression.apply(lowest))
