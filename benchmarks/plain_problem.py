@@ -46,6 +46,7 @@ import bo_tuner as bt
 from bo_tuner.backends.function import FunctionBackend
 from bo_tuner.methods.protocol import Method
 from bo_tuner.methods.registry import METHODS
+from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.sizing import first_budget
 from bo_tuner.study.study import Study
 from bo_tuner.tuning.driver import Driver
@@ -134,7 +135,7 @@ class Problem:
     ) -> dict[str, float]:
         """Return its value, and how far it is beyond each limit."""
         begin = time.process_time()
-        x = np.array([parameters[f"x{k}"] for k in range(self._problem.dimension)])
+        x = self._point(parameters)
         beyond = self._problem.constraint(x) if self._problem.number_of_constraints else ()
         value = float(self._problem(x))
         if all(each <= 0.0 for each in beyond):
@@ -148,8 +149,10 @@ class Problem:
         """Return the value, free of noise, of a parameter set; infinite without one."""
         if parameters is None:
             return np.inf
-        x = np.array([parameters[f"x{k}"] for k in range(self._problem.dimension)])
-        return float(self._problem(x))
+        return float(self._problem(self._point(parameters)))
+
+    def _point(self, parameters: Mapping[str, Any]) -> Array:
+        return np.array([parameters[f"x{k}"] for k in range(self._problem.dimension)])
 
     def _spread(self) -> float:
         """Return the interquartile range over the search space."""
@@ -271,8 +274,8 @@ def main() -> None:
         raise SystemExit(f"error: the functions are those of {SUITE_PACKAGE}; pip install it")
     warnings.simplefilter("ignore")
     optimizers = [name for name in present() if name in (arguments.optimizers or (OWN, *PEERS))]
-    packages = [PEERS[name][0] for name in PEERS]
-    now = provenance((*OTHER_PACKAGES, SUITE_PACKAGE, *dict.fromkeys(packages)))
+    packages = dict.fromkeys(package for package, _ in PEERS.values())
+    now = provenance((*OTHER_PACKAGES, SUITE_PACKAGE, *packages))
     results = known([arguments.result, *arguments.also])
 
     def write() -> None:

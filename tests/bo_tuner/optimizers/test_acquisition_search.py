@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bo_tuner.acquisition.acquisition import Acquisition
+from bo_tuner.models.compression import NO_COMPRESSION
 from bo_tuner.optimizers.bayesian import AcquisitionSearch
 
 WIDTH = 1e-3
@@ -27,6 +28,7 @@ def surrogates(dimension):
     point[0, 0] = BEST - 0.01
     model = SimpleNamespace(
         points=point,
+        compression=NO_COMPRESSION,
         predict=lambda x: (np.zeros(len(x)), np.ones(len(x))),
         predict_mean=lambda x: np.zeros(len(x)),
     )

@@ -259,5 +259,5 @@ def best_at_data(model: Model, feasible: NDArray[np.bool_]) -> float | None:
     """
     if not feasible.any():
         return None
-    mean, _ = model.predict(model.points[feasible])
-    return float(mean.min())
+    lowest = model.predict_mean(model.points[feasible]).min()
+    return float(model.compression.apply(lowest))

@@ -24,7 +24,7 @@ def ascend(
     Parameters
     ----------
     objective : callable
-        Maps positions, shape (m, d), to values, shape (m,); -inf excludes a position.
+        Maps positions, shape (m, d), to values, shape (m,); -inf or NaN excludes a position.
     start : ndarray, shape (d,)
         An admissible position with a finite value.
     repair : callable
@@ -49,10 +49,9 @@ def ascend(
         # Inwards, so that the cube is not left.
         steps = np.where(position > 0.5, -STEP, STEP)
         asked = repair(np.vstack([position, position + np.diag(steps)]))
-        values = np.nan_to_num(objective(asked), nan=-np.inf)
+        values = np.fmax(objective(asked), lowest)
         if values[0] > highest:
             best, highest = asked[0].copy(), float(values[0])
-        values = np.maximum(values, lowest)
         return -float(values[0]), (values[0] - values[1:]) / steps
 
     limits = {"maxiter": iterations, "maxfun": 2 * iterations}

@@ -166,15 +166,15 @@ class Boundary(Method):
         search = AcquisitionSearch(
             provable(models, self.ahead), space, self.acquisition, rng, narrow=leaves_gaps(study)
         )
-        x = space.to_cube(best.trial.parameters)[None]
-        search.incumbent = float(model.predict(x)[0][0])
+        cost = float(study.objective.to_cost(best.objective))
+        search.incumbent = float(model.compression.apply(cost))
         maximum = search.maximize()
         if maximum.log_gain is None:
             return None
+        x = space.to_cube(best.trial.parameters)[None]
         complete = EvaluationState.COMPLETE
         evaluations = sum(e.outcome.state is complete for e in best.trial.evaluations)
         noise = float(np.sqrt(model.variance_of_run(x)[0] / evaluations))
-        cost = float(study.objective.to_cost(best.objective))
         return Outlook(cost, float(np.exp(maximum.log_gain)), noise)
 
     def answer_search(

@@ -171,9 +171,11 @@ class SafeOptimization(BayesianOptimization[PooledSurrogates]):
         self._in_the_way = ALL_TRIED
         trust, kept = trust_after(self.study, self.trials), self._kept
         search = AcquisitionSearch(surrogates, self.space, self._acquisition, rng)
-        if surrogates.objective is not None:
+        model = surrogates.objective
+        if model is not None:
             points = self.space.cube_of(trial.parameters for trial in kept)
-            search.incumbent = float(surrogates.objective.predict(points)[0].min())
+            lowest = model.predict_mean(points).min()
+            search.incumbent = float(model.compression.apply(lowest))
         goal = search.maximize().position
         reach = Reach.of(self.study, kept, self._how.travel, trust)
         safe_set = SafeSet(surrogates, trust * self._how.risk)
